@@ -28,16 +28,6 @@ from pointing_analysis.replay.gap_stepping import HOLD, GapStepper
 Stamps = IntArray
 REPORT = 5000
 """Ticks from one report of the progress of a replay to the next."""
-#: topic -> columns of the measurement vector (22) of the reference telescope
-MEASUREMENT: Mapping[str, slice] = {
-    "isolator/accel": slice(0, 6),
-    "m1/accel": slice(6, 12),
-    "m2/accel": slice(12, 18),
-    "camera/los": slice(18, 20),
-    "fsm/strain_gauge": slice(20, 22),
-}
-#: topic -> columns of the command vector (8)
-COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
 
 
 @dataclass(frozen=True)
@@ -72,10 +62,6 @@ class LoopLayout:
     def of(self, topics: Sequence[str]) -> IntArray:
         """Columns of some topics among the joined values, in their order."""
         return np.concatenate([np.arange(self.size)[self.columns[name]] for name in topics])
-
-
-REFERENCE_LAYOUT = LoopLayout(MEASUREMENT, ("camera/los",), tuple(MEASUREMENT), ("isolator/accel",), COMMAND)
-"""Of the reference telescope."""
 
 
 class EstimatorCore(Protocol):
@@ -138,7 +124,7 @@ class Replayed:
     estimate: FloatArray
     command_stamp: Stamps
     command: FloatArray
-    layout: LoopLayout = REFERENCE_LAYOUT
+    layout: LoopLayout
     sampled: Stamps = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def topics(self) -> dict[str, tuple[Stamps, FloatArray]]:
@@ -199,7 +185,7 @@ def _complete_ticks(run: Run, layout: LoopLayout) -> tuple[Stamps, int, int]:
     return read_only(stamp), period, max((last - first) // period + 1 - never_sent - len(stamp), 0)
 
 
-def sensors(run: Run, layout: LoopLayout = REFERENCE_LAYOUT) -> Sensors:
+def sensors(run: Run, layout: LoopLayout) -> Sensors:
     """Join the sensors of a run by stamp.
 
     Parameters
@@ -249,8 +235,8 @@ def replay(
     run: Run,
     estimator: EstimatorCore,
     controller: ControllerCore,
+    layout: LoopLayout,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    layout: LoopLayout = REFERENCE_LAYOUT,
     changes: tuple[LawChanges, LawChanges] = (UNCHANGED, UNCHANGED),
 ) -> Replayed:
     """Step observer and controller on the sensors of a run, as the nodes do, from the zero state.
@@ -262,8 +248,8 @@ def replay(
     ----------
     run : with the sensor topics
     estimator, controller : both are reset first
-    progress : called with (ticks done, all ticks) every :data:`REPORT` ticks
     layout : topics that are read and written
+    progress : called with (ticks done, all ticks) every :data:`REPORT` ticks
     changes : of observer and controller
     """
     sensed, observed, measured = sensors(run, layout), layout.of(layout.observer), layout.of(layout.controller)

@@ -7,11 +7,9 @@ import re
 from collections.abc import Iterable, Iterator
 
 import pytest
-from los_testbed.config.topics import TOPICS
 from support.packages import FOLDERS, ROOT, files_of, tree
 
 from pointing_analysis.indices.telescope_values import DEFAULTS
-from pointing_analysis.replay.replay import COMMAND, MEASUREMENT
 from titop_plant import interface
 from titop_plant.telescope.load import REFERENCE, load_telescope
 
@@ -135,8 +133,3 @@ def test_rate_and_tick_are_one() -> None:
     assert interface.DT * interface.RATE == 1.0
     assert interface.TICK_NS * interface.RATE == 1_000_000_000
     assert (interface.ESTIMATES, interface.TRUTH) == (2, 2)
-
-
-def test_the_analysis_has_the_columns_of_the_topics() -> None:
-    for vector, table in (("measurement", MEASUREMENT), ("command", COMMAND)):
-        assert table == {topic.name: topic.columns for topic in TOPICS if topic.vector == vector}

@@ -42,7 +42,7 @@ def test_noise_has_the_predicted_variance() -> None:
     telescope, models = load_telescope(), RunParts(RunConfig()).models
     whole = with_sensors(assembled_telescope().system, telescope)
     ports = {"inputs": ("fsm_command", "pma_force", *DISTURBANCES), "outputs": (*MEASURED, "los_controlled")}
-    data, tones = whole.select(**ports).at(POINT), no_tones()
+    data, tones = whole.select(**ports).at(POINT), no_tones(22)
     noise = telescope.to_mapping()["sensors"]
     camera, gauge = ([noise[f"{name}_noise"]] * 2 for name in ("camera", "strain_gauge"))
     sensors = SensorModel(np.r_[np.tile(noise["accelerometer_noise"], 3), camera, gauge], np.zeros(22), 20, 0.0, 3)
@@ -143,7 +143,7 @@ def test_the_rounding_of_the_laws_is_far_below_the_margin_of_the_proofs(stage: s
             sums[k] = np.maximum(sums[k], matrices[k] @ np.abs(np.concatenate([state, u])))
     errors = [matrix.shape[1] * ROUNDOFF * found for matrix, found in zip(matrices, sums)]
     loop = parts.tone_model().loop
-    _, v, f, p, _ = state_parts(loop.plant_order, k_fsm.order, k_pma.order)
+    _, v, f, p, _ = state_parts(loop.plant_order, k_fsm.order, k_pma.order, loop.ports)
     added = np.zeros(len(loop.hold))
     added[f], added[p] = errors[0][: k_fsm.order], errors[1][: k_pma.order]
     forces = errors[1][k_pma.order :] if stage in FORCE_STAGES else np.zeros(COMMANDS - ESTIMATES)

@@ -33,9 +33,6 @@ from lftkit.errors import InputError
 from titop_plant.telescope.telescope import Telescope
 from titop_plant.telescope.weights import rpe_weight, weight_amplitudes
 
-REFERENCE_CHANNELS = 22
-"""Disturbance inputs of the reference telescope: four wheels and two array drives."""
-
 MODE_WIDTH = 0.04
 """Wheels whose speeds differ by less than this share are taken to be at the same mode."""
 
@@ -62,7 +59,7 @@ class Tones:
     wheel: NDArray[np.int64]
 
 
-def no_tones(inputs: int = REFERENCE_CHANNELS) -> Tones:
+def no_tones(inputs: int) -> Tones:
     """An empty set, for a plant with so many disturbance inputs."""
     return Tones(np.zeros(0), np.zeros((inputs, 0), complex), np.zeros(0), np.zeros(0, dtype=np.int64))
 
@@ -184,7 +181,7 @@ def design_tones(telescope: Telescope, plant: FrequencyResponse, rng: np.random.
     return _tones(rows, inputs)
 
 
-def given_tones(table: Sequence[Sequence[float]], inputs: int = REFERENCE_CHANNELS) -> Tones:
+def given_tones(table: Sequence[Sequence[float]], inputs: int) -> Tones:
     """Tones of fixed frequency from plain numbers.
 
     Parameters

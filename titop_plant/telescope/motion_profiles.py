@@ -20,16 +20,13 @@ from lftkit.support.input_files import read_text
 from lftkit.support.input_limits import LINES
 from titop_plant.physical_settings import PROFILES
 
-REFERENCE_WHEELS = 4
-"""Wheels of the reference telescope."""
-
 BLEND = 0.25
 """Share of a trapezoidal profile in which the rates rise, and in which they fall."""
 
 BLEND_KNOTS = 50
 
 
-def columns(wheels: int = REFERENCE_WHEELS) -> tuple[str, ...]:
+def columns(wheels: int) -> tuple[str, ...]:
     """Header of a CSV file for so many wheels: s, rad, rad/s.
 
     Examples
@@ -161,7 +158,7 @@ def read_csv(path: Path, what: str, choices: Iterable[str]) -> tuple[list[str], 
     return [name.strip() for name in lines[0]] if lines else [], lines[1:]
 
 
-def read_profile(path: Path, wheels: int = REFERENCE_WHEELS) -> MotionProfile:
+def read_profile(path: Path, wheels: int) -> MotionProfile:
     """Profile of a CSV file with the header :func:`columns` for so many wheels.
 
     Raises

@@ -86,7 +86,7 @@ def test_the_sensitivity_is_the_inverse_return_difference(system, telescope, pai
     S = loop.sensitivities(loop.at(w), loop.point(values)[None])[0][:2, :2]
     plant = system.at(values)
     n = plant.A.shape[0]
-    one = step_matrix(plant, no_tones())
+    one = step_matrix(plant, no_tones(22))
     z = np.exp(1j * w * 1e-3)
     state = np.linalg.solve(z * np.eye(n) - one[:n, :n], one[:n, n : n + 2])
     held = one[n : n + 22, n : n + 2] + one[n : n + 22, :n] @ state

@@ -22,7 +22,6 @@ from los_loop.continuous_loop import ContinuousLoop, continuous_open_loop
 from los_loop.implemented_loop import LoopMetric
 from los_loop.open_loop import OpenLoop
 from titop_plant.blocks.rotation import rotation
-from titop_plant.disturbances.wheel_and_drive_tones import REFERENCE_CHANNELS
 from titop_plant.interface import COMMAND_PORTS, COMMANDED, DT, FORCES, MEASURED, MIRROR, MIRROR_STAGES, PLATFORM
 from titop_plant.physical_settings import ANGLE
 from titop_plant.telescope.control_plant import control_plant, disturbances_of
@@ -72,7 +71,7 @@ def test_the_entry_is_that_of_the_tangent_of_half_the_angle() -> None:
 def test_responses_to_disturbances_are_those_of_the_plant_at_the_parameters(count: int, open_loop: OpenLoop) -> None:
     """The plant that the expression of the telescope gives at numbers, without any channel: few points, and many."""
     at, system, omega = points(count), open_loop.system, np.array([0.05, 0.74, 7.4, 85.0, 399.2, 2500.0])
-    found = [open_loop.closed_over(lft, at)[:, :, :REFERENCE_CHANNELS] for lft in open_loop.at(omega)]
+    found = [open_loop.closed_over(lft, at)[:, :, :-COMMANDS] for lft in open_loop.at(omega)]
     sizes = weight_amplitudes(open_loop.telescope, omega)
     for k in (0, 1, 2, 3, count - 1):
         plant = system.at(open_loop.values(at[k]))
@@ -92,7 +91,7 @@ def test_responses_are_those_of_all_channels_of_the_telescope(omega: float, open
     into = slice(q + COMMANDS, None)
     whole = LftResponse(G[:q, :q], G[q:, :q], G[:q, into], G[q:, into]).closed(delta.astype(complex))
     expected = whole * weight_amplitudes(open_loop.telescope, np.array([omega]))[0]
-    found = open_loop.closed_over(open_loop.at(np.array([omega]))[0], at)[:, :, :REFERENCE_CHANNELS]
+    found = open_loop.closed_over(open_loop.at(np.array([omega]))[0], at)[:, :, :-COMMANDS]
     for rows in (slice(0, 18), slice(18, 20), slice(20, 22), slice(22, 24)):
         size = np.linalg.norm(expected[:, rows], axis=(1, 2))
         assert np.all(np.linalg.norm((found - expected)[:, rows], axis=(1, 2)) <= 1e-9 * size)

@@ -49,7 +49,7 @@ def test_the_matrices_step_like_plant_estimator_and_controller(
     rng = np.random.default_rng(0)
     error, state = 1e-3 * rng.standard_normal(22), rng.standard_normal(10)
     sensors = SensorModel(np.zeros(22), error, frame_ticks, 0.0, 0)
-    plant = Plant(ConstantStep(plant_step(data, no_tones()), state, np.zeros(0)), sensors, np.full(8, 1e9))
+    plant = Plant(ConstantStep(plant_step(data, no_tones(22)), state, np.zeros(0)), sensors, np.full(8, 1e9))
     estimator = estimator_of(k_fsm)
     of_law = basis.get("los_sensitivity", of_telescope)
     controller = controller_of(k_pma, stage, los_sensitivity=of_law, fsm_authority=1e9, pma_authority=1e9)

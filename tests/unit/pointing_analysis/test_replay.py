@@ -17,6 +17,15 @@ from pointing_analysis.replay.gap_stepping import FILLS, GAP_LIMITS, HOLD, LINE,
 
 N, FRAME = 2000, 20
 START, MS = 1_700_000_000 * 10**9, 10**6
+MEASUREMENT = {
+    "isolator/accel": slice(0, 6),
+    "m1/accel": slice(6, 12),
+    "m2/accel": slice(12, 18),
+    "camera/los": slice(18, 20),
+    "fsm/strain_gauge": slice(20, 22),
+}
+COMMAND = {"fsm/command": slice(0, 2), "pma/command": slice(2, 8)}
+LAYOUT = replay.LoopLayout(MEASUREMENT, ("camera/los",), tuple(MEASUREMENT), ("isolator/accel",), COMMAND)
 
 
 class Observer:
@@ -82,14 +91,14 @@ def record(path: Path, missed: tuple[int, ...] = (), drop: tuple[int, ...] = ())
         held[:18], held[20:] = y[i, :18], y[i, 20:]
         last[:2], last[2:] = out, y[i, :6]
     stamps = START + MS * np.arange(N)
-    signals = {name: y[:, columns] for name, columns in replay.MEASUREMENT.items()}
+    signals = {name: y[:, columns] for name, columns in MEASUREMENT.items()}
     signals["camera/los"] = y[frames, 18:20]
     signals["los_estimate"] = estimate[done]
-    signals |= {name: command[done][:, columns] for name, columns in replay.COMMAND.items()}
+    signals |= {name: command[done][:, columns] for name, columns in COMMAND.items()}
     signals["truth/los"] = 1e-6 * rng.standard_normal((N, 2))
-    given = dict.fromkeys(replay.MEASUREMENT, stamps)
+    given = dict.fromkeys(MEASUREMENT, stamps)
     given |= {"camera/los": stamps[frames], "truth/los": stamps}
-    given |= dict.fromkeys(("los_estimate", *replay.COMMAND), stamps[done])
+    given |= dict.fromkeys(("los_estimate", *COMMAND), stamps[done])
     return write_bag(path, signals, stamps=given, start=START)
 
 
@@ -100,7 +109,7 @@ def record(path: Path, missed: tuple[int, ...] = (), drop: tuple[int, ...] = ())
 )
 def test_replay_is_the_recording_bit_by_bit(tmp_path: Path, missed, drop) -> None:
     run = Run.open(record(tmp_path / "bag", missed, drop))
-    replayed = replay.replay(run, Observer(), Law())
+    replayed = replay.replay(run, Observer(), Law(), LAYOUT)
     comparison = replay.compare(run, replayed)
     assert comparison.identical, str(comparison)
     assert {d.topic for d in comparison.differences} == {"los_estimate", "fsm/command", "pma/command"}
@@ -109,10 +118,10 @@ def test_replay_is_the_recording_bit_by_bit(tmp_path: Path, missed, drop) -> Non
 
 def test_one_bit_is_noticed(tmp_path: Path) -> None:
     run = Run.open(record(tmp_path / "bag"))
-    replayed = replay.replay(run, Observer(), Law())
+    replayed = replay.replay(run, Observer(), Law(), LAYOUT)
     changed = replayed.estimate.copy()
     changed[1234, 1] = np.nextafter(changed[1234, 1], np.inf)
-    altered = replay.Replayed(replayed.stamp, changed, replayed.command_stamp, replayed.command)
+    altered = replay.Replayed(replayed.stamp, changed, replayed.command_stamp, replayed.command, LAYOUT)
     comparison = replay.compare(run, altered)
     assert not comparison.identical
     wrong = next(d for d in comparison.differences if d.topic == "los_estimate")
@@ -122,10 +131,10 @@ def test_one_bit_is_noticed(tmp_path: Path) -> None:
 
 def test_another_observer_differs_and_has_its_own_knowledge_error(tmp_path: Path) -> None:
     run = Run.open(record(tmp_path / "bag"))
-    other = replay.replay(run, Observer(pole=0.5), Law())
+    other = replay.replay(run, Observer(pole=0.5), Law(), LAYOUT)
     comparison = replay.compare(run, other)
     assert [d.topic for d in comparison.differences if d.identical] == ["pma/command"]
-    own = replay.replay(run, Observer(), Law())
+    own = replay.replay(run, Observer(), Law(), LAYOUT)
     errors = [knowledge_error_of(run, r.stamp, r.estimate, transient=0.2).values for r in (own, other)]
     with pytest.raises(
         ValueError, match="an estimate and an angle of the mirror must have stamps of truth/los, got none"
@@ -143,18 +152,18 @@ def test_bag_that_lacks_a_sensor_sample_is_not_identical(tmp_path: Path) -> None
     signals["m1/accel"] = np.delete(signals["m1/accel"], 800, axis=0)
     stamps["m1/accel"] = np.delete(stamps["m1/accel"], 800)
     run = Run.open(write_bag(tmp_path / "less", signals, stamps=stamps))
-    comparison = replay.compare(run, replay.replay(run, Observer(), Law()))
+    comparison = replay.compare(run, replay.replay(run, Observer(), Law(), LAYOUT))
     assert not comparison.identical
     assert comparison.incomplete == 1
 
 
 def test_sensors_alone_are_enough_to_drive_the_cores(tmp_path: Path) -> None:
     whole = Run.open(record(tmp_path / "whole"))
-    names = [*replay.MEASUREMENT]
+    names = [*MEASUREMENT]
     signals = {name: whole[name].values for name in names}
     stamps = {name: whole[name].stamp for name in names}
     run = Run.open(write_bag(tmp_path / "sensors", signals, stamps=stamps))
-    replayed = replay.replay(run, Observer(), Law())
+    replayed = replay.replay(run, Observer(), Law(), LAYOUT)
     assert np.array_equal(replayed.estimate, whole["los_estimate"].values[:, :2])
     assert "neither estimates nor commands" in str(replay.compare(run, replayed))
 

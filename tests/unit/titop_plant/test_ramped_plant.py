@@ -96,10 +96,10 @@ def test_energy_balance_of_a_free_response_while_parameters_vary(stretch: float)
     interval = node_interval(profile, DT)
 
     def matrices(time: float) -> np.ndarray:
-        return step_matrix(gyroscope(float(profile.speeds(time)[0]), 250.0**2 + stretch * time), no_tones())
+        return step_matrix(gyroscope(float(profile.speeds(time)[0]), 250.0**2 + stretch * time), no_tones(22))
 
     nodes = node_matrices(profile, interval, DT, matrices)
-    tones = MovingTones(profile, no_tones())
+    tones = MovingTones(profile, no_tones(22))
     start = np.array([1.0, 0.5, 0.0, 100.0])
     plant = Plant(RampedStep(nodes, interval, tones, start), SILENT, np.ones(8))
     measured = np.empty((10001, 22))
@@ -159,7 +159,7 @@ def test_files_that_are_no_profile(text: str, message: str, tmp_path: Path) -> N
     path = tmp_path / "p.csv"
     path.write_text(text.replace("HEAD", "time,theta,wheel_speed_1,wheel_speed_2,wheel_speed_3,wheel_speed_4"))
     with pytest.raises(ValueError, match=message):
-        read_profile(path)
+        read_profile(path, 4)
 
 
 def test_modes_over_time_are_those_at_the_speeds_of_that_time() -> None:

@@ -98,7 +98,8 @@ def without_a_sample(recorded, path):
     """Of the line of sight, which no controller reads."""
     run = Run.open(recorded)
     signals = {name: (run[name].stamp, run[name].values) for name in run.topics}
-    signals["truth/los"] = tuple(np.delete(part, 1500, axis=0) for part in signals["truth/los"])
+    stamps, values = signals["truth/los"]
+    signals["truth/los"] = np.delete(stamps, 1500), np.delete(values, 1500, axis=0)
     given = {k: v if isinstance(v, str) else json.dumps(v) for k, v in run.parameters.items()}
     files = {name: ("application/json", data) for name, data in run.attachments.items()}
     with BagWriter(path, {"los_testbed": given}, files) as bag:

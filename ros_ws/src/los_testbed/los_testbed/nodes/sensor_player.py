@@ -37,7 +37,7 @@ from los_testbed.run.processes.ros_variables import DOMAIN_VARIABLE, domain_of
 from pointing_analysis.read.mcap.records import BagError
 from pointing_analysis.read.messages.message_types import IMAGE
 from pointing_analysis.read.run import Run
-from pointing_analysis.replay.replay import Replayed
+from pointing_analysis.replay.replay import LoopLayout, Replayed
 from titop_plant.interface import TICK_NS
 
 ANSWERS = (LOS_ESTIMATE, FSM_COMMAND, PMA_COMMAND)
@@ -77,7 +77,8 @@ class Played:
         fsm = self.answers.get(FSM_COMMAND.name, nothing)
         pma = self.answers.get(PMA_COMMAND.name, (np.empty(0, np.int64), np.empty((0, 6))))
         both, i, j = np.intersect1d(fsm[0], pma[0], assume_unique=True, return_indices=True)
-        return Replayed(stamp, estimate, both, np.hstack([fsm[1][i], pma[1][j]]))
+        written = LoopLayout({}, (), (), (), {topic.name: topic.columns for topic in (FSM_COMMAND, PMA_COMMAND)})
+        return Replayed(stamp, estimate, both, np.hstack([fsm[1][i], pma[1][j]]), written)
 
 
 def play(run: Run, domain: int | None, timeout: float, progress: Callable[[int, int], None]) -> Played:

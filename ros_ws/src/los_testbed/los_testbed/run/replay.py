@@ -322,7 +322,7 @@ def drive(run: Run, chosen: Controllers, progress: Callable[[int, int], None]) -
         Outputs of observer or controller are not finite.
     """
     with one_thread(), np.errstate(all="ignore"):
-        replayed = replay.replay(run, chosen.estimator, chosen.controller, progress, chosen.layout, chosen.changes)
+        replayed = replay.replay(run, chosen.estimator, chosen.controller, chosen.layout, progress, chosen.changes)
     _check_finite("observer", {"los_estimate": replayed.estimate}, replayed.stamp, run)
     _check_finite("controller", {"command": replayed.command}, replayed.command_stamp, run)
     return replayed

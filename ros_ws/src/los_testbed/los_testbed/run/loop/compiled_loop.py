@@ -150,10 +150,11 @@ def prepare() -> bool:
     """
     if kernel() is None:
         return False
-    ports, one = load_telescope().loop_ports.used_by(), 1.0
+    reference, one = load_telescope(), 1.0
+    ports, still = reference.loop_ports.used_by(), np.zeros(len(reference.wheels))
     k_fsm, k_pma = ports.of_law("k_fsm"), ports.of_law("k_pma")
     matrix, start = np.zeros((ports.measurements + TRUTH, ports.commands)), np.zeros(0)
-    moving = MovingTones(linear_profile(0.0, 0.0, np.zeros(4), np.zeros(4), 1.0), no_tones())
+    moving = MovingTones(linear_profile(0.0, 0.0, still, still, 1.0), no_tones(reference.channels))
     constant = ConstantStep(whole_step(matrix, np.zeros(0, complex), 0), start, np.zeros(0))
     sensors = SensorModel(np.zeros(ports.measurements), np.zeros(ports.measurements), 1, 0.0, 0)
     none = np.zeros((0, 0))

@@ -162,7 +162,7 @@ def _difference(run: Run, parts: RunParts) -> str:
     estimator, controller, ticks = parts.estimator(), parts.controller(), parts.config.fade_ticks
     changes = changes_of(run, "estimator", estimator, ticks), changes_of(run, "controller", controller, ticks)
     layout = layout_of(parts.used["k_fsm"], parts.used["k_pma"])
-    replayed = replay.replay(run, estimator, controller, layout=layout, changes=changes)
+    replayed = replay.replay(run, estimator, controller, layout, changes=changes)
     (done, missed), sampled = _counts(run), replayed.sampled
     recorded = int(sampled[-1] - sampled[0]) // TICK_NS + 1
     if recorded != done and (math.isinf(end) or recorded > done):
