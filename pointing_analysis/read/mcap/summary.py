@@ -50,6 +50,16 @@ def checksum_before(stream: BinaryIO, end: int) -> int:
     return checksum
 
 
+def may_lack_summary(stream: BinaryIO) -> bool:
+    """Whether a file has a footer that names no summary, or none with a checksum, as the format allows."""
+    stream.seek(max(stream.seek(0, os.SEEK_END) - _TAIL, 0))
+    tail = stream.read(_TAIL)
+    if len(tail) < _TAIL or tail[-len(MAGIC) :] != MAGIC or tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size):
+        return False
+    start, _, checksum = _FOOTER.unpack_from(tail, RECORD.size)
+    return not start or not checksum
+
+
 @dataclass
 class SummarySection:
     """Places of records.

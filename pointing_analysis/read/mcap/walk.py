@@ -53,7 +53,7 @@ from pointing_analysis.read.mcap.records import (
     read_side_record,
     with_article,
 )
-from pointing_analysis.read.mcap.summary import SummarySection, checksum_before, read_summary
+from pointing_analysis.read.mcap.summary import SummarySection, checksum_before, may_lack_summary, read_summary
 from pointing_analysis.read.mcap.unbound import Unbound
 
 MAX_RATIO, MAX_SPARE = 100, 1 << 30
@@ -232,6 +232,8 @@ class _Walk:
             return None
         block = block_of(self.info, chunk.content, indexed, self.where, frame.at, len(packed.data))
         self.info.unchecked += 0 if block is None or packed.checksum else len(block.heads)
+        if indexed and packed.checksum and checked and block is not None and not index_agrees(block, indexed):
+            self.info.note(self.where, frame.at, "the index of a chunk is not that of its messages")
         proved = chunk.proved and (followed or bool(packed.checksum))
         return block if proved or block is None else self._unproved(frame, block)
 
@@ -290,8 +292,8 @@ class _Walk:
         return False
 
     def _data_records_after(self, at: int) -> None:
-        """Records after the end-of-data record of a file with manifests, which other readers may use."""
-        if self.unbound.bound and self.unbound.summary is None:
+        """The summary, and records after the end of the data of a file with manifests: other readers may use both."""
+        if self.unbound.summary is None and (self.unbound.bound or not may_lack_summary(self.stream)):
             self.info.note(self.where, at, "the summary is damaged or missing")  # other readers may use it all the same
         for frame in self.framing.frames(at) if self.unbound.bound else ():
             if frame.op in (OP_MESSAGE, OP_CHUNK, OP_MANIFEST, OP_METADATA, OP_ATTACHMENT, OP_INDEX, OP_DATA_END):

@@ -18,6 +18,7 @@ from fuzz.fuzz_profile import examples
 from fuzz.mutations import MUTATIONS, Mutation
 from hypothesis import given
 from hypothesis import strategies as st
+from los_testbed.bags.check import check_bag
 from los_testbed.bags.repair import repair_bag
 from mcap.writer import CompressionType, Writer
 from support.command_line import refused
@@ -320,3 +321,41 @@ def test_a_bag_that_was_cut_off_is_not_judged_as_whole(bags: dict[str, tuple[Pat
     found = check_as_after_repair(damaged(bags, "zstd", [Mutation("cut", 0.6, 0.0, 1, b"")]))
     assert found is not None and found.open_end and found.verdicts[0].status == "not enough data"
     assert any("the number of missing samples at its end is not known" in problem for problem in found.problems)
+
+
+def rewritten(path: Path, content: bytes, **options: Any) -> bytes:
+    """Messages of a file, written by the library of the format with other options."""
+    path.mkdir(exist_ok=True)
+    with (path / "m_0.mcap").open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        schema = writer.register_schema(KIND, "ros2msg", DEFINITION)
+        channel = writer.register_channel("/los", "cdr", schema)
+        for k in range(N):
+            writer.add_message(channel, START + k * STEP, content, START + k * STEP)
+        writer.finish()
+    return (path / "m_0.mcap").read_bytes()
+
+
+def test_damage_behind_the_data_and_in_an_index_is_seen(tmp_path: Path) -> None:
+    """No checksum of a message covers them; readers by index go astray where the bag was called whole."""
+    from fuzz.mutations import records
+
+    content = struct.pack("<4siII", b"\0\1\0\0", 0, 0, 1) + b"\0" * 4 + struct.pack("<dd", 1e-6, 2e-6)
+    for options in ({}, {"enable_crcs": False}, {"use_summary_offsets": False, "use_statistics": False}):
+        rewritten(tmp_path / "bag", content, **options)
+        assert check_bag(tmp_path / "bag/m_0.mcap").code == 0, options
+    data = rewritten(tmp_path / "bag", content)
+    by_kind: dict[int, list[tuple[int, int]]] = {}
+    for begin, end in records(data):
+        by_kind.setdefault(data[begin], []).append((begin, end))
+    (end_of_data,), (footer,) = by_kind[15], by_kind[2]
+    rng = np.random.default_rng(0)
+    for begin, end in (footer, (end_of_data[1], footer[0]), by_kind[7][0]):
+        for place in rng.integers(begin, end, 20):
+            changed = bytearray(data)
+            changed[place] ^= 1 << int(rng.integers(8))
+            (tmp_path / "bag/m_0.mcap").write_bytes(changed)
+            assert check_bag(tmp_path / "bag/m_0.mcap").code, (begin, int(place))
+    (tmp_path / "bag/m_0.mcap").write_bytes(data[: end_of_data[1]])
+    assert check_bag(tmp_path / "bag/m_0.mcap").code == 1

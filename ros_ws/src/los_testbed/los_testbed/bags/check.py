@@ -232,7 +232,7 @@ def _all_agree(info: FileInfo) -> bool:
 def _digests(infos: list[FileInfo]) -> BagCheckRow:
     chunks, agree = sum(max(info.chunks, info.manifests) for info in infos), sum(info.digests for info in infos)
     if not any(info.manifests for info in infos):
-        return BagCheckRow("digests of chunks", "none", "no manifests: recorded by another program")
+        return BagCheckRow("digests of chunks", "none", "no manifests, as in a bag of another program")
     refuted = [text for info in infos for text in info.contradictions if not text.endswith(OTHER_DIGEST)]
     text = f"{agree} of {chunks} agree"
     if refuted:
@@ -247,7 +247,7 @@ def _whole_file(infos: list[FileInfo]) -> BagCheckRow:
     """Of every byte up to the footers."""
     if not all(info.stated for info in infos):
         foreign = not any(info.manifests for info in infos)
-        return BagCheckRow(WHOLE_FILE, "none", "none: recorded by another program" if foreign else NO_DIGEST)
+        return BagCheckRow(WHOLE_FILE, "none", "none, as in a bag of another program" if foreign else NO_DIGEST)
     if all(info.agrees for info in infos):
         which = ", ".join(info.stated.hex()[:16] for info in infos)
         return BagCheckRow(
