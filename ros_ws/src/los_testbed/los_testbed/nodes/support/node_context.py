@@ -46,6 +46,7 @@ from los_testbed.run.loop.scheduling import (
 )
 from los_testbed.run.processes.node_launch import EVENTS_VARIABLE
 from los_testbed.run.processes.ros_variables import check_variables
+from pointing_analysis.command.exit_codes import ExitCode
 
 CHANGING = "set_parameters", "set_parameters_atomically"
 """Services of every node that change the run. Life-cycle services are created by a library below rclpy without
@@ -116,6 +117,7 @@ class NodeContext:
         self.process: ProcessContext = ProcessContext(name, arguments) if beside is None else beside.process
         self._first = beside is None
         self._next_alive = 0.0
+        self.code: int = ExitCode.FINISHED
         managed = name in MANAGED
         self.node = ManagedNode(name, namespace=NAMESPACE) if managed else rclpy.create_node(name, namespace=NAMESPACE)
         self.config = declare_config(self.node, NAMES.get(name, ()))
@@ -276,6 +278,7 @@ class NodeContext:
         for topic, node in news:
             self.event("second_publisher", topic=topic, publisher=node)
             if not self.process.tells:
+                self.code = ExitCode.RESTARTED
                 self.node.get_logger().error(f"{topic} must have one publisher, got a second one: node {node}")
 
     def close(self) -> None:
@@ -309,7 +312,7 @@ def run_node(name: str, arguments: Sequence[str] | None, body: Callable[[NodeCon
     context = None
     try:
         context = NodeContext(name, sys.argv[1:] if arguments is None else arguments)
-        return body(context)
+        return body(context) or context.code
     except (InvalidHandle, ExternalShutdownException):
         return 0 if context is not None and context.stop else 1
     except (ValueError, RuntimeError, OSError) as error:
