@@ -88,7 +88,7 @@ class ClusterSettings(AlgorithmSettings):
     largest : how many times the largest cluster of the record is added
     few : clusters below which it is added more often, in inverse proportion to their number
     fewest : blocks of a record, the longest in which a cluster is sought
-    compared : lengths of blocks and limits, together, at which one is sought: by chance none has one
+    chance : that the largest sum of blocks of one length is beyond the expected one without a cluster
     beyond : factor above that of the correlated values from which exceedances come in clusters
     between : factor between the numbers of exceedances of the further limits above which clusters are sought, and
         how many times as many exceedances as the limit the lowest of them has at most
@@ -98,7 +98,7 @@ class ClusterSettings(AlgorithmSettings):
     largest: float = 10.0
     few: float = 20.0
     fewest: int = 8
-    compared: int = 32
+    chance: float = 1e-3
     beyond: float = 2.0
     between: int = 8
     usual: tuple[float, float] = (0.1, 0.9)
@@ -264,9 +264,7 @@ class IndependentSamples:
         variance = share * (1.0 - share)
         factor = sums.factor(variance, n / self.correlated, certain=certain)
         clusters = share * n / factor if factor > self.settings.clusters.beyond * self.explained else math.inf
-        seek = self.settings.clusters
-        largest = sums.largest_cluster(variance, self.explained, seek.fewest, seek.compared)
-        return _Exceedances(factor, largest, clusters)
+        return _Exceedances(factor, sums.largest_cluster(share, self.explained, self.settings.clusters), clusters)
 
 
 @dataclass(frozen=True)
@@ -350,22 +348,24 @@ class BlockSums:
         counts = (blocks >= (self.settings.sure if sure is None else sure)) | beyond
         return float((factor * (1.0 if certain else inflation(free, self.settings.tail)))[counts].max(initial=0.0))
 
-    def largest_cluster(self, variance: float, explained: float, fewest: int, compared: int = 1) -> float:
+    def largest_cluster(self, share: float, explained: float, settings: ClusterSettings) -> float:
         """Samples of the largest cluster: beyond the largest sum that is expected of correlated samples.
 
-        The expected one is that of a normal distribution with the correction for its skewness (Cornish and Fisher).
+        These come in groups at random: a Poisson distribution of groups, each of as many samples as give the sums of
+        the blocks their scatter.
 
         Parameters
         ----------
-        variance : of an independent sample
+        share : of the samples that exceed
         explained : factor by which the correlation of the values makes the sums of blocks scatter more
-        fewest : blocks of the longest length in which a cluster is sought
-        compared : largest sums of which the largest is asked
+        settings : of clusters
         """
-        chosen = self.blocks >= fewest
-        z = np.sqrt(2.0 * np.log(compared * self.blocks[chosen]))
-        expected = z * np.sqrt(explained * variance * self.samples[chosen]) + explained * ((z**2 - 1.0) / 6.0 + 1.0)
-        return float(np.max(self.largest[chosen] - expected, initial=0.0))
+        from scipy import special
+
+        chosen = self.blocks >= settings.fewest
+        mean, group = share * self.samples[chosen], explained * (1.0 - share)
+        groups = np.ceil(special.pdtrik(1.0 - settings.chance / self.blocks[chosen], mean / group))
+        return float(np.max(self.largest[chosen] - (group * np.maximum(groups, 1.0) - mean), initial=0.0))
 
     def power(self, fewest: int, most: int) -> float:
         """Power of the length with which the scatter of blocks grows beyond that of white noise.
