@@ -18,6 +18,14 @@ from pointing_analysis.indices.synthetic import write_bag
 from pointing_analysis.read.run import Run
 from pointing_analysis.replay import replay
 
+LAYOUT = replay.LoopLayout(
+    columns={"camera/los": slice(0, 2), "fsm/strain_gauge": slice(2, 4), "isolator/accel": slice(4, 10)},
+    held=("camera/los",),
+    observer=("camera/los", "fsm/strain_gauge"),
+    controller=("isolator/accel",),
+    commands={"fsm/command": slice(0, 2), "pma/command": slice(2, 8)},
+)
+
 
 class CameraOnly:
     """Holds the last camera frame minus the mirror's contribution; does not use the accelerometers."""
@@ -29,9 +37,9 @@ class CameraOnly:
         self.los = np.zeros(2)
 
     def step(self, measurement, out):
-        frame = measurement[18:20]
+        frame, mirror = measurement[:2], measurement[2:]
         if np.isfinite(frame).all():
-            self.los = frame - 0.1 * measurement[20:22]
+            self.los = frame - 0.1 * mirror
         out[:] = self.los
 
 
@@ -59,7 +67,7 @@ def synthetic(path):
 
 with tempfile.TemporaryDirectory() as folder:
     run = Run.open(sys.argv[1] if len(sys.argv) > 1 else synthetic(Path(folder) / "bag"))
-    replayed = replay.replay(run, CameraOnly(), MirrorLaw())
+    replayed = replay.replay(run, CameraOnly(), MirrorLaw(), LAYOUT)
     print(replay.compare(run, replayed))
     recorded = radial(knowledge_error(run).values)
     print(f"knowledge error of the recorded estimate: {np.sqrt(np.nanmean(recorded**2)) / RAD_PER_MAS:.1f} mas rms")
