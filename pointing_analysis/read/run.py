@@ -27,7 +27,7 @@ from pointing_analysis.read.messages.topic_columns import CAMERA, KNOWN, Column,
 from pointing_analysis.read.recorded_sensors import sensors_of
 from pointing_analysis.read.run_end import run_end
 from pointing_analysis.read.topic import NANO, Topic
-from pointing_analysis.read.unsent import OF_EVERY_TICK
+from pointing_analysis.read.unsent import OF_EVERY_TICK, topics_of_every_tick
 
 MEMORY_LIMIT = 6_000_000_000
 
@@ -159,10 +159,17 @@ class Run:
         expected = self._expected(topic)
         if to_its_end and expected is not None:
             after = max(expected - before - topic.span, after, 0)
-        whole = name == "truth/los" and self._window == WHOLE and not self._read.cut
-        unsent = run_end(self.parameters).unsent if whole else 0
-        topic = replace(topic, lost_before=before, lost_after=after, unsent_after=unsent)
+        topic = replace(topic, lost_before=before, lost_after=after, unsent_after=self._unsent_after(topic))
         return replace(topic, open_end=to_its_end and self._read.cut and expected is None)
+
+    def _unsent_after(self, topic: Topic) -> int:
+        """Samples of the line of sight that a run has not sent behind its last ones; of a rig it is the camera's."""
+        if topic.name not in ("truth/los", CAMERA) or self._window != WHOLE or self._read.cut:
+            return 0
+        ticks, rate = run_end(self.parameters).unsent, self.parameters.get("rate_hz")
+        if topic.name != CAMERA:
+            return ticks
+        return math.floor(ticks / rate / topic.period + 1e-6) if is_number(rate) and rate > 0 < topic.period else 0
 
     def _lost_ends(self, topic: Topic) -> tuple[int, int]:
         """Messages before the first and after the last one that the bag knows to be lost."""
@@ -275,7 +282,8 @@ class Run:
         """Ticks from the first to the last one that all topics of the plant have, with known losses; None of a part."""
         if self._window != WHOLE:
             return None
-        regular = [topic for name in OF_EVERY_TICK if name in self and len(topic := self[name]) and topic.period > 0]
+        names = [name for name in topics_of_every_tick(self.parameters) if name in self]
+        regular = [topic for name in names if len(topic := self[name]) and topic.period > 0]
         if not regular:
             return 0
         first = max(topic.grid_start for topic in regular)

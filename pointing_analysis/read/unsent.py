@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +23,11 @@ MAX_GAPS, MAX_GAP = 1000, 10_000
 
 OF_EVERY_TICK = ("truth/los", "isolator/accel")
 """Topics of the plant with a sample of every tick that was sent."""
+
+
+def topics_of_every_tick(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+    """Topics that show which ticks were sent; a device may measure the line of sight for a part of a run."""
+    return tuple(name for name in OF_EVERY_TICK if name != "truth/los" or not parameters.get("device"))
 
 
 def unsent(run: Recording, name: str) -> int:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from pointing_analysis.formatting.number_text import digits
 from pointing_analysis.formatting.tables import Marked, TextTable, texts
+from pointing_analysis.indices.errors import on_camera
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.read.recording import Recording
 from pointing_analysis.read.run import Run
@@ -337,6 +338,9 @@ def _terms(exposure: str) -> TextTable:
 def _origin(runs: Sequence[Recording]) -> str:
     """Source of the line of sight."""
     if all(isinstance(run, Run) for run in runs):
-        return "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
+        if not any(map(on_camera, runs)):
+            return "Line of sight of the controlled telescope, from the true line of sight recorded in the bag."
+        which = "" if all(map(on_camera, runs)) else ", where a device gives no true one"
+        return f"Line of sight of the controlled telescope, from the camera, with its noise{which}."
     names = dict.fromkeys(str(run.parameters.get("line_of_sight", run.shown(LOS))) for run in runs)
     return f"Line of sight: {'; '.join(names)}."

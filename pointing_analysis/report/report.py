@@ -17,7 +17,7 @@ import numpy as np
 from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
 from pointing_analysis.files.structured_text import is_number
-from pointing_analysis.indices.errors import performance_error
+from pointing_analysis.indices.errors import on_camera, performance_error
 from pointing_analysis.indices.motion import motion_of
 from pointing_analysis.indices.telescope_values import telescope_value
 from pointing_analysis.read.mapped_arrays import GrowingArray, by_parts, common_rows, parts
@@ -99,8 +99,9 @@ def view(
 
 
 def intervals_us(run: Recording) -> FloatArray:
-    """Intervals between the publications of the truth topic [us]; empty where the bag only repeats the stamps."""
-    stamp, sent = run["truth/los"].stamp, run["truth/los"].published
+    """Intervals between publications of every tick [us]; empty where the bag only repeats the stamps."""
+    topic = run["isolator/accel" if on_camera(run) else "truth/los"]
+    stamp, sent = topic.stamp, topic.published
     if len(sent) < 3 or all((sent[p] - stamp[p] == sent[0] - stamp[0]).all() for p in parts(len(sent))):
         return np.empty(0)
     return by_parts(lambda later, earlier: (later - earlier) / 1e3, sent[1:], sent[:-1])

@@ -12,6 +12,7 @@ import numpy as np
 
 from lftkit.errors import InputError
 from pointing_analysis.arrays import FloatArray
+from pointing_analysis.files.structured_text import is_number
 from pointing_analysis.formatting.number_text import digits, number, percent, with_unit
 from pointing_analysis.image.optics import optics_of
 from pointing_analysis.indices import metrics
@@ -21,6 +22,7 @@ from pointing_analysis.indices.errors import (
     SETTLING,
     ErrorSeries,
     knowledge_error,
+    on_camera,
     performance_error,
 )
 from pointing_analysis.indices.motion import read_motion
@@ -420,7 +422,7 @@ def summarise(
         loop=str(run.parameters.get("loop", "")),
         mode=str(run.parameters.get("mode", "")),
         scenario=scenario_of(run),
-        ticks=round((series.start + series.duration) / series.dt),
+        ticks=round((series.start + series.duration) / _tick(run, series)),
         duration=series.start + series.duration,
         transient=series.start,
         window=window,
@@ -436,7 +438,7 @@ def summarise(
         problems=tuple(problems),
         losses=run.losses,
         contradictions=run.contradictions,
-        open_end=run["truth/los"].open_end,
+        open_end=series.open_end,
         budget=budget,
         found=found,
         sensors=sensors,
@@ -445,6 +447,12 @@ def summarise(
         sampling=str(run.parameters.get(SAMPLING, "")),
         conditions=conditions_of(run),
     )
+
+
+def _tick(run: Recording, series: ErrorSeries) -> float:
+    """Period of the loop [s]; of a recording without one, of the line of sight."""
+    rate = run.parameters.get("rate_hz")
+    return 1.0 / rate if on_camera(run) and is_number(rate) and rate > 0.0 else series.dt
 
 
 def _lines(

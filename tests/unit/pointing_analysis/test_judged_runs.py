@@ -329,3 +329,21 @@ def test_a_brief_start_up_behind_the_usual_one_leaves_a_run_judged(tmp_path: Pat
     rpe = parse("prob(rms RPE(20 ms) < 100 mas) >= 0.95 at 95 % confidence")
     found = judge_settled(rpe, bag(tmp_path / "a", noise(seconds, 5) * size[:, None], start_up=MEASURED))
     assert found.verdict.status == "not compliant"
+
+
+def test_a_rig_that_failed_lacks_the_frames_up_to_the_planned_end(tmp_path: Path) -> None:
+    """Its camera stands for the line of sight: 4 of 10 s were "compliant", nothing missing."""
+    from pointing_analysis.report.report import report_content
+
+    frames = {"camera/los": 10.0 * MAS * noise(4.0, 1)[::20], "isolator/accel": np.zeros((4000, 6))}
+    ticks = {"ticks": "4000", "planned_ticks": "10000"}
+    requirement = parse("prob(|APE| < 100 mas) >= 0.9 at 60 % confidence")
+    for number, (failure, status) in enumerate((({"failure": "read failed"}, "not enough data"), ({}, "compliant"))):
+        known = {"device": "my:Rig", "duration": 10.0, "rate_hz": 1000, "mode": "realtime"}
+        known |= {"statistics": {"plant": ticks | failure}}
+        run = Run.open(write_bag(tmp_path / str(number), frames, periods={"camera/los": 20}, parameters=known))
+        verdict = judge(requirement, [run], 0.0)
+        assert verdict.status == status and verdict.missing == (300 if failure else 0)
+        text = str(report_content([run], requirements=[requirement]))
+        assert "from the camera, with its noise" in text and "true line of sight recorded" not in text
+        assert summarise(run, requirements=[requirement]).ticks == pytest.approx(10_000 if failure else 4000, abs=20)

@@ -341,7 +341,8 @@ def _lost(losses: Sequence[TopicLoss], arrived: Mapping[str, Arrivals]) -> BagCh
     if missing:
         what = f"{counted(missing, 'message')} missing between the stamps: not recorded, or removed since"
         return BagCheckRow("lost messages", "missing", what + beside)
-    return BagCheckRow("lost messages", "agrees", "none" + beside)
+    state: State = "none" if unknown == len(arrived) else "agrees"
+    return BagCheckRow("lost messages", state, f"none{beside}" if state == "agrees" else beside.removeprefix("; "))
 
 
 def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
@@ -354,6 +355,8 @@ def _times(arrived: Mapping[str, Arrivals]) -> BagCheckRow:
     )
     irregular = sum(topic.period is None for topic in arrived.values())
     beside = f"; gaps not judged of {counted(irregular, 'topic')} without a regular rate" if irregular else ""
+    if not parts and irregular == len(arrived):
+        return BagCheckRow("times of the messages", "none", beside.removeprefix("; "))
     return BagCheckRow("times of the messages", "irregular" if parts else "agrees", text + beside)
 
 

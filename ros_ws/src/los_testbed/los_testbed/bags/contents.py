@@ -20,7 +20,7 @@ from pointing_analysis.read.messages.channel_types import channel_types
 from pointing_analysis.read.messages.message_types import COLUMNS
 from pointing_analysis.read.messages.ros_definitions import HEADER, short_name
 from pointing_analysis.read.run_end import run_end
-from pointing_analysis.read.unsent import OF_EVERY_TICK
+from pointing_analysis.read.unsent import topics_of_every_tick
 
 
 class Contents:
@@ -95,7 +95,7 @@ class Contents:
         if not is_number(rate) or not rate > 0:
             return None
         usual = {str(name): str(key) for key, name in remapped.items()} if isinstance(remapped, dict) else {}
-        ends = tuple(f"/{name}" for name in OF_EVERY_TICK)
+        ends = tuple(f"/{name}" for name in topics_of_every_tick(parameters))
         lost = max((loss.missing for loss in losses if usual.get(loss.topic, loss.topic).endswith(ends)), default=0)
         spans = [span for topic, span in self.stamps.items() if usual.get(topic, topic).endswith(ends)]
         if not spans:
