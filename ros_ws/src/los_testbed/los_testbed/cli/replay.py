@@ -33,7 +33,8 @@ DIFFERENT = 1
 REPLAY_EXAMPLES = """Drive controllers with the sensors of a bag.
 
 With the recorded controllers, the replay reproduces the recorded estimates and commands bit for bit if the bag holds
-every sample that the loop used (exit code 1 if not). The bag is complete where it is whole, too, as `bag verify` finds,
+every sample that the loop used (exit code 1 if not; also of a rig, whose frames are used when they come and have the
+stamps of their exposure). The bag is complete where it is whole, too, as `bag verify` finds,
 and has all ticks of its plan. With other controllers it gives their estimates, knowledge errors
 and commands. The recorded telescope does not respond to those commands, so a replay has no verdict: `analyse BAG
 --requirements FILE` judges the recorded line of sight, and `run --k-fsm FILE` that of another controller.
