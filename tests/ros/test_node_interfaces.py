@@ -174,6 +174,8 @@ def test_a_node_that_has_ended_is_not_killed_by_the_second_signal_of_a_launch(mo
     """`ros2 launch` sends SIGINT to each node, and the terminal to the group: the first one decides the exit code."""
 
     class Context:
+        code = 0
+
         def __init__(self, name, arguments):
             signal.signal(signal.SIGINT, lambda number, frame: None)
 

@@ -77,8 +77,12 @@ class Played:
         fsm = self.answers.get(FSM_COMMAND.name, nothing)
         pma = self.answers.get(PMA_COMMAND.name, (np.empty(0, np.int64), np.empty((0, 6))))
         both, i, j = np.intersect1d(fsm[0], pma[0], assume_unique=True, return_indices=True)
-        written = LoopLayout({}, (), (), (), {topic.name: topic.columns for topic in (FSM_COMMAND, PMA_COMMAND)})
-        return Replayed(stamp, estimate, both, np.hstack([fsm[1][i], pma[1][j]]), written)
+        sensed, written = (
+            {topic.name: topic.columns for topic in topics} for topics in (SENSORS, (FSM_COMMAND, PMA_COMMAND))
+        )
+        framed = tuple(topic.name for topic in SENSORS if topic.framed)
+        layout = LoopLayout(sensed, framed, tuple(sensed), (), written)
+        return Replayed(stamp, estimate, both, np.hstack([fsm[1][i], pma[1][j]]), layout)
 
 
 def play(run: Run, domain: int | None, timeout: float, progress: Callable[[int, int], None]) -> Played:
