@@ -50,14 +50,21 @@ def checksum_before(stream: BinaryIO, end: int) -> int:
     return checksum
 
 
+def _footer(stream: BinaryIO) -> tuple[int, int, bytes] | None:
+    """Place of the summary, its checksum, and the footer up to that; None without a footer that is whole."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(size - _TAIL, 0))
+    tail = stream.read(_TAIL)
+    if tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size) or tail[RECORD.size + _FOOTER.size :] != MAGIC:
+        return None
+    start, _, checksum = _FOOTER.unpack_from(tail, RECORD.size)
+    return start, checksum, tail[: RECORD.size + 16]
+
+
 def may_lack_summary(stream: BinaryIO) -> bool:
     """Whether a file has a footer that names no summary, or none with a checksum, as the format allows."""
-    stream.seek(max(stream.seek(0, os.SEEK_END) - _TAIL, 0))
-    tail = stream.read(_TAIL)
-    if len(tail) < _TAIL or tail[-len(MAGIC) :] != MAGIC or tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size):
-        return False
-    start, _, checksum = _FOOTER.unpack_from(tail, RECORD.size)
-    return not start or not checksum
+    footer = _footer(stream)
+    return footer is not None and 0 in footer[:2]
 
 
 @dataclass
@@ -83,19 +90,15 @@ class SummarySection:
 
 def read_summary(stream: BinaryIO, info: FileInfo, where: str) -> SummarySection | None:
     """Read the summary into `info`; None without one that is whole."""
-    size = stream.seek(0, os.SEEK_END)
-    if size < _TAIL + len(MAGIC):
+    end, footer = stream.seek(0, os.SEEK_END) - _TAIL, _footer(stream)
+    if footer is None:
         return None
-    stream.seek(size - _TAIL)
-    tail = stream.read(_TAIL)
-    start, _, checksum = _FOOTER.unpack_from(tail, RECORD.size)
-    if tail[: RECORD.size] != RECORD.pack(OP_FOOTER, _FOOTER.size) or not 0 < start < size - _TAIL:
-        return None
-    if tail[-len(MAGIC) :] != MAGIC or size - start > MAX_SUMMARY or not checksum:
+    start, checksum, head = footer
+    if not checksum or not 0 < start < end or end - start > MAX_SUMMARY:
         return None
     stream.seek(start)
-    data = stream.read(size - _TAIL - start)
-    if zlib.crc32(tail[: RECORD.size + 16], zlib.crc32(data)) != checksum:
+    data = stream.read(end - start)
+    if zlib.crc32(head, zlib.crc32(data)) != checksum:
         return None
     section, at = SummarySection(at=start), 0
     try:
