@@ -34,10 +34,10 @@ REPLAY_EXAMPLES = """Drive controllers with the sensors of a bag.
 
 With the recorded controllers, the replay reproduces the recorded estimates and commands bit for bit if the bag holds
 every sample that the loop used (exit code 1 if not; also of a rig, whose frames are used when they come and have the
-stamps of their exposure). The bag is complete where it is whole, too, as `bag verify` finds,
-and has all ticks of its plan. With other controllers it gives their estimates, knowledge errors
-and commands. The recorded telescope does not respond to those commands, so a replay has no verdict: `analyse BAG
---requirements FILE` judges the recorded line of sight, and `run --k-fsm FILE` that of another controller.
+stamps of their exposure). The bag is complete where it is whole, too, as `bag verify` finds, and has all samples and
+all ticks of its plan. With other controllers it gives their estimates, knowledge errors and commands. The recorded
+telescope does not respond to those commands, so a replay has no verdict: `analyse BAG --requirements FILE` judges the
+recorded line of sight, and `run --k-fsm FILE` that of another controller.
 
 **Examples**
 
@@ -155,6 +155,7 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
 
     check_ros(domain)
     from los_testbed.nodes.sensor_player import play
+    from los_testbed.run.replay_ports import layout_of, recorded_ports
     from pointing_analysis.requirements.summary import METADATA as REQUIREMENTS
 
     with Progress("sensors to ROS [ticks]", equal=True) as bar:
@@ -166,7 +167,9 @@ def _to_ros(console: Console, run: Run, output: Path | None, domain: int | None,
     content["answers"] = {name: len(stamps) for name, (stamps, _) in played.answers.items()}
     content["identical"] = None
     if played.answers:
-        comparison = compare(run, played.replayed())
+        laws = recorded_ports(run).used_by()
+        layout = layout_of(laws.of_law("k_fsm"), laws.of_law("k_pma"))
+        comparison = compare(run, played.replayed(layout))
         content["identical"] = comparison.identical
         console.print(f"commands of the nodes against the recording: {comparison}", soft_wrap=True, highlight=False)
     if output is not None:

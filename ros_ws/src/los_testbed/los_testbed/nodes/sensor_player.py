@@ -70,18 +70,13 @@ class Played:
     answers: dict[str, Signal]
     warnings: tuple[str, ...]
 
-    def replayed(self) -> Replayed:
-        """The answers in the form of a replay; commands on the ticks that have both of them."""
+    def replayed(self, layout: LoopLayout) -> Replayed:
+        """The answers in the form of a replay with a layout; commands on the ticks that have both of them."""
         nothing = np.empty(0, np.int64), np.empty((0, 2))
         stamp, estimate = self.answers.get(LOS_ESTIMATE.name, nothing)
         fsm = self.answers.get(FSM_COMMAND.name, nothing)
         pma = self.answers.get(PMA_COMMAND.name, (np.empty(0, np.int64), np.empty((0, 6))))
         both, i, j = np.intersect1d(fsm[0], pma[0], assume_unique=True, return_indices=True)
-        sensed, written = (
-            {topic.name: topic.columns for topic in topics} for topics in (SENSORS, (FSM_COMMAND, PMA_COMMAND))
-        )
-        framed = tuple(topic.name for topic in SENSORS if topic.framed)
-        layout = LoopLayout(sensed, framed, tuple(sensed), (), written)
         return Replayed(stamp, estimate, both, np.hstack([fsm[1][i], pma[1][j]]), layout)
 
 
