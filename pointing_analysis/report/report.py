@@ -100,7 +100,10 @@ def view(
 
 def intervals_us(run: Recording) -> FloatArray:
     """Intervals between publications of every tick [us]; empty where the bag only repeats the stamps."""
-    topic = run["isolator/accel" if on_camera(run) else "truth/los"]
+    name = "isolator/accel" if on_camera(run) else "truth/los"
+    if name not in run:
+        return np.empty(0)
+    topic = run[name]
     stamp, sent = topic.stamp, topic.published
     if len(sent) < 3 or all((sent[p] - stamp[p] == sent[0] - stamp[0]).all() for p in parts(len(sent))):
         return np.empty(0)
